@@ -438,26 +438,3 @@ fn a_new_baseline_in_the_future_does_not_make_throws_outdated() {
     machine.monitor.tick(now, &settings);
     assert!(!dated(&mut machine.monitor, 2));
 }
-
-/// The daemon is off when a maintenance window ends. Throws from after its end count, though they arrive days later.
-#[test]
-fn throws_after_a_maintenance_that_ended_while_the_daemon_was_off_count() {
-    let settings = Settings::default();
-    let at = |hour: i64| "2026-03-01T12:00:00Z".parse::<Timestamp>().unwrap() + SignedDuration::from_hours(hour);
-    let mut monitor = MachineMonitor::new("21");
-    let mut throw_no = 0;
-    let mut is_outdated = |monitor: &mut MachineMonitor, started_at, received_at| {
-        throw_no += 1;
-        let throw = ThrowRef { boot_id: "a".to_owned(), throw_no };
-        monitor.date(&throw, started_at, Some(received_at), false, &settings).is_outdated
-    };
-    for hour in -20..-5 {
-        let started_at = at(hour);
-        is_outdated(&mut monitor, started_at, started_at + SignedDuration::from_secs(7));
-    }
-    let start = Command::MaintenanceStart { until: at(0), by: "A. Person".into(), why: "motor".into() };
-    monitor.command(&start, at(-4), &settings).unwrap();
-    monitor.tick(at(60), &settings);
-    assert!(is_outdated(&mut monitor, at(-2), at(61)));
-    assert!(!is_outdated(&mut monitor, at(10), at(61)));
-}

@@ -19,6 +19,7 @@ mod instruments;
 mod intermittent;
 mod loaded;
 mod logger;
+mod maintenance;
 mod memory;
 mod open;
 mod operational;

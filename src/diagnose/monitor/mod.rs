@@ -133,9 +133,7 @@ impl MachineMonitor {
             *maintenance.until.insert(until)
         });
         if let Some(until) = ends.filter(|until| *until <= now) {
-            self.end_maintenance(Actor::default(), now);
-            // Throws that were made while the daemon was off, after the end of the window, count.
-            self.in_service_since = Some(until);
+            self.end_maintenance(Actor::default(), until, now);
         }
         self.in_service_since = self.in_service_since.filter(|since| *since <= now);
         let (in_service, has_thrown) = (self.maintenance.is_none(), self.order > 0 || self.unread.is_some());
@@ -245,7 +243,7 @@ impl MachineMonitor {
                 self.alarms.set_out_of_service(true, actor, now);
             }
             Command::MaintenanceEnd { .. } if self.maintenance.is_none() => return Err(CommandError::NotInMaintenance),
-            Command::MaintenanceEnd { .. } => self.end_maintenance(actor, now),
+            Command::MaintenanceEnd { .. } => self.end_maintenance(actor, now, now),
         }
         Ok(self.alarms.take_events())
     }
@@ -282,9 +280,10 @@ impl MachineMonitor {
         }
     }
 
-    fn end_maintenance(&mut self, actor: Actor, now: Timestamp) {
+    /// Throws made after `until` count. It is before `now` if the daemon was off when the window ended.
+    fn end_maintenance(&mut self, actor: Actor, until: Timestamp, now: Timestamp) {
         self.maintenance = None;
-        self.in_service_since = Some(now);
+        self.in_service_since = Some(until);
         self.alarms.set_out_of_service(false, actor, now);
         self.forget_recent(now);
         self.operation.reset();

@@ -258,8 +258,8 @@ impl Operation {
         streak(&mut own.very_slow, longer_pct > settings.slow_throw_critical_pct);
         let (slow, very_slow) = (own.slow, own.very_slow);
         streak(&mut self.fast_enough, longer_pct < settings.slow_throw_pct * (1.0 - settings.deadband_pct / 100.0));
-        let is_of_one = self.sides[1 - direction.side()].slow == 0;
-        let direction = is_of_one.then_some(direction);
+        let other_is_slow = self.sides[1 - direction.side()].slow > 0;
+        let direction = (!other_is_slow).then_some(direction);
         let event = |severity| {
             let event =
                 step.event(Cause::SlowThrow, severity, text::slow(step.name, direction, longer_pct, has_position));
@@ -271,7 +271,7 @@ impl Operation {
         } else if slow >= SLOW_IN_A_ROW && !explained {
             let event = event(Severity::Warning);
             step.raise(event);
-        } else if self.fast_enough >= settings.off_delay_throws && self.sides.iter().all(|side| side.slow == 0) {
+        } else if self.fast_enough >= settings.off_delay_throws && !other_is_slow {
             step.clear(Cause::SlowThrow, |name| text::machine(name, text::FAST_AGAIN));
         }
     }
@@ -427,8 +427,8 @@ impl Operation {
     /// Lets an alarm about throws that are not evaluated stay until half of the next throws of each direction are.
     pub(crate) fn wait_for_evaluated(&mut self) {
         for own in &mut self.sides {
-            // Too few for the caveat about frequent rejections.
-            own.rejections = 0x7f;
+            // One rejection fewer than the caveat about frequent ones needs.
+            own.rejections = (1 << (OFTEN_REJECTED - 1)) - 1;
         }
     }
 
