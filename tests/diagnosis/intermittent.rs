@@ -55,6 +55,23 @@ fn a_large_intermittent_fault_needs_fewer_throws() {
     }
 }
 
+/// Dry friction raises all three coefficients: with a soft toe drive b0 and a0 by two thirds of the size.
+#[test]
+fn an_intermittent_dry_friction_is_no_other_part() {
+    for leak in [0.25, 0.67] {
+        for seed in 0..LIVES {
+            let mut machine = Machine::after(180, 66_000 + seed, Scatter::USUAL);
+            let dry = Vector3::new(leak, 1.0 + leak, leak) * 1.4_f64.ln();
+            let first = (1..=100).find_map(|throw| {
+                let fault = if throw % 5 == 0 { dry } else { Vector3::zeros() };
+                machine.feed(fault).events.into_iter().next()
+            });
+            let first = first.unwrap_or_else(|| panic!("leak {leak}, seed {seed}: no alarm"));
+            assert_eq!(first.cause, Cause::Friction, "leak {leak}, seed {seed}: {}", first.text);
+        }
+    }
+}
+
 /// The mean of all throws would say that a fault in every fifth throw is hardly there.
 #[test]
 fn the_present_size_of_an_intermittent_fault_is_that_of_its_throws() {

@@ -128,6 +128,8 @@ impl DriftAlarms {
         }
         let names_spring = drift.attribution.as_ref().is_some_and(|found| found.cause() == Cause::Stiffness);
         evidence.other_name &= !(self.opposite && cause == Cause::Unattributed && names_spring);
+        // A change that may be the weather's gets no alarm of its own, so it must not end another one.
+        evidence.other_name &= weather == Claim::Named || drift.origin.is_instrument() || drift.is_alarmed();
         if self.intermittent.is_rising() || alarms.rule(cause) == Some(Rule::Intermittent) {
             // Two faulty throws in a row are no drift yet, so an alarm waits longer.
             evidence.patience += LEVELS_FOLLOW;
@@ -195,7 +197,7 @@ impl DriftAlarms {
             (Transition::Raise(_), Some(event)) => _ = step.raise(event),
             (Transition::Turn(_), Some(event)) => step.alarms.raise_anew(Rule::Usual, event),
             (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
-            (Transition::Clear { left }, _) => {
+            (Transition::Clear(left), _) => {
                 let raised_pct = step.alarms.find_active(cause).and_then(|alarm| alarm.last.change_pct);
                 // A smaller change that the site shares, or one in the other sense, does not hide a repair.
                 let explains = |pct: f64| raised_pct.is_none_or(|raised| pct / raised > 0.5);

@@ -38,6 +38,15 @@ pub(crate) enum Claim {
     Named,
 }
 
+/// Size of a change as part of its limit.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Left {
+    /// In either sense.
+    pub(crate) size: f64,
+    /// In the sense of the alarm; 0 if the change has the opposite sense.
+    pub(crate) in_sense: f64,
+}
+
 /// Evidence of a throw for and against an alarm about a cause.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[expect(clippy::struct_excessive_bools, reason = "independent findings about one throw")]
@@ -54,8 +63,8 @@ pub(crate) struct AlarmEvidence {
     /// Whether the size, in the sense of the alarm, is below half of the limit, and plus two standard deviations below
     /// the limit.
     pub(super) likely_health: bool,
-    /// The size in either sense, as part of the limit.
-    pub(super) size: f64,
+    /// The present size.
+    pub(super) left: Left,
     /// Whether no drift is detected, or its size is below the limit by the deadband.
     pub(crate) below: bool,
     /// Whether another cause explains the drift.
@@ -73,10 +82,8 @@ pub(crate) enum Transition {
     Escalate,
     /// The alarm continues with the opposite sign: a fall became a rise above the limit, or a rise a fall.
     Turn(Severity),
-    /// The alarm ends. `left`: the size in either sense, as part of the limit.
-    Clear {
-        left: f64,
-    },
+    /// The alarm ends.
+    Clear(Left),
     /// Another cause explains the drift.
     Withdraw,
 }
@@ -166,7 +173,7 @@ impl Condition {
         } else if severity > active {
             Transition::Escalate
         } else {
-            ending.transition(evidence.size, settings)
+            ending.transition(evidence.left, settings)
         };
         *self = Self::Raised { onset, since_raised: since_raised.unwrap_or_default(), ending };
         transition
@@ -208,13 +215,13 @@ impl Ending {
         streak(&mut self.turned, evidence.turned);
     }
 
-    fn transition(&self, left: f64, settings: &Settings) -> Transition {
+    fn transition(&self, left: Left, settings: &Settings) -> Transition {
         let at_least = |throws: u32| if self.restless { throws.max(settings.hold_throws) } else { throws };
         if self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW))
             || self.likely_healthy >= at_least(settings.off_delay_throws.max(LONGEST_WINDOW))
             || self.below >= settings.hold_throws
         {
-            Transition::Clear { left }
+            Transition::Clear(left)
         } else if self.other >= at_least(LONGEST_WINDOW) {
             Transition::Withdraw
         } else {
@@ -232,7 +239,7 @@ mod tests {
         let settings = Settings::default();
         let mut condition = Condition::Raised { onset: Beginning::default(), since_raised: 0, ending: Box::default() };
         let mut step = || condition.step(evidence, Some(Severity::Warning), &settings);
-        (1..=300).find(|_| matches!(step(), Transition::Clear { .. }))
+        (1..=300).find(|_| matches!(step(), Transition::Clear(_)))
     }
 
     #[test]
@@ -245,7 +252,7 @@ mod tests {
                 condition.reset();
             }
             let mut step = || condition.step(plain, Some(Severity::Warning), &settings);
-            let ended = (1..=300).find(|_| matches!(step(), Transition::Clear { .. }));
+            let ended = (1..=300).find(|_| matches!(step(), Transition::Clear(_)));
             assert_eq!(ended, Some(if is_reset { LEVELS_FOLLOW } else { settings.hold_throws }));
         }
     }

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use statrs::function::beta::checked_beta_reg;
 
-use super::{CLOSE, Explanation, direction_of, single};
+use super::{CLOSE, Explanation, Fit, PLAIN_LEAKS, fit, single};
 use crate::diagnose::{
     Cause, Settings,
     statistics::{LastValues, Level, SparseValues, is_default, sym3, to_f32},
@@ -176,28 +176,17 @@ impl Intermittent {
         };
         let (one_in, mean, count) = tests.find_map(shows)?;
         let covariance = of_one_throw / count;
-        let mut parts = Cause::PHYSICAL.map(|cause| single(cause, &mean, &covariance, settings));
-        let misfit = |part: &Explanation| {
-            let model = settings.model_error * part.size;
-            let covariance = covariance + Matrix3::from_diagonal_element((0.5 * model).powi(2));
-            let effect = direction_of(part.cause).unwrap_or_default() * part.size;
-            sym3::inverse(&covariance).map_or(f64::INFINITY, |u| ((mean - effect).transpose() * u * (mean - effect)).x)
-        };
-        parts.sort_by(|a, b| misfit(a).total_cmp(&misfit(b)));
-        let [best, second, ..] = parts;
-        let is_clear = misfit(&second) - misfit(&best) > CLOSE;
-        let cause = if is_clear { best.cause } else { Cause::Unattributed };
-        Some(IntermittentFault { one_in, explanation: best, cause })
+        let [best, second, ..] = ranked(&mean, &covariance, settings);
+        let explanation = best.parts[0];
+        let is_clear = second.score - best.score > CLOSE;
+        let cause = if is_clear { explanation.cause } else { Cause::Unattributed };
+        Some(IntermittentFault { one_in, explanation, cause })
     }
 
     /// Size of a fault by `cause` in the last departures that it explains; `None` without one, or without a part.
     pub(super) fn size(&self, cause: Cause, of_one_throw: &Matrix3<f64>, settings: &Settings) -> Option<Level> {
         let departures = self.recent.last(COUNTED[1]).map(|(_, d)| Vector3::from(d.map(f64::from)));
-        let is_of_cause = |departure: &Vector3<f64>| {
-            let part = |cause| single(cause, departure, of_one_throw, settings).relevance(settings);
-            let largest = Cause::PHYSICAL.into_iter().max_by(|a, b| part(*a).total_cmp(&part(*b)));
-            largest == Some(cause)
-        };
+        let is_of_cause = |departure: &Vector3<f64>| ranked(departure, of_one_throw, settings)[0].includes(cause);
         let faulty: Vec<_> = departures.filter(is_of_cause).collect();
         let count = faulty.len() as f64;
         let mean = faulty.iter().sum::<Vector3<f64>>() / count;
@@ -247,6 +236,13 @@ impl Intermittent {
         let (shape, exposure) = (past + size.prior.0, self.past.1 + size.prior.1);
         checked_beta_reg(count as f64, shape, throws / (throws + exposure)).unwrap_or(1.0)
     }
+}
+
+/// Explanations of a departure with this covariance by each cause alone, the best first.
+fn ranked(departure: &Vector3<f64>, covariance: &Matrix3<f64>, settings: &Settings) -> [Fit<1>; 4] {
+    let mut fits = Cause::PHYSICAL.map(|cause| fit(PLAIN_LEAKS, [cause], departure, covariance, settings));
+    fits.sort_by(|a, b| a.score.total_cmp(&b.score));
+    fits
 }
 
 /// Least probability of the present number of departures, at the healthy rate, that shows the end of the fault.

@@ -20,7 +20,7 @@ use nalgebra::{Matrix3, Vector3};
 
 pub(super) use alarms::{DriftAlarms, Onset};
 pub(super) use attribution::{Attribution, CLOSE, DECISIVE, Naming, Rival};
-pub(super) use condition::{Beginning, Condition, Ending};
+pub(super) use condition::{Beginning, Condition, Ending, Left};
 pub use course::LimitForecast;
 pub(super) use course::{Course, Point};
 pub(super) use evidence::{Known, MotorEvidence};
@@ -165,7 +165,7 @@ impl Drift {
             || self.attribution.as_ref().is_some_and(|attribution| {
                 matches!(attribution.naming, Naming::One(_) | Naming::Opposite(_))
                     && !attribution.includes(cause)
-                    && attribution.relevance > 1.0
+                    && self.matters()
             });
         let levels = self.levels.iter().flatten().filter(|window| window.shows(cause));
         // A level that is missing, or that the temperature hides, does not count as healthy.
@@ -200,7 +200,7 @@ impl Drift {
             patience: named.map_or(0, |attribution| self.patience(attribution)),
             plain_health: is_shown && bound < HEALTHY_BELOW,
             likely_health: is_shown && in_sense < HEALTHY_BELOW && bound < 1.0,
-            size,
+            left: Left { size, in_sense },
             below: is_shown && (self.attribution.is_none() || size < deadband),
             other_name: other,
             turned: false,

@@ -66,12 +66,13 @@ pub(super) enum Logger {
 pub(super) struct Streaks([u32; 3]);
 
 impl Streaks {
-    /// Counts a throw in which something `holds` or does not.
+    /// Counts a throw in which something `holds` or does not. If the direction is unknown, a throw in which it holds
+    /// may be one of either direction: it counts for both.
     fn count(&mut self, direction: Option<Direction>, holds: bool) {
         let [.., machine] = &mut self.0;
         streak(machine, holds);
-        if let Some(direction) = direction {
-            streak(&mut self.0[direction.side()], holds);
+        for own in sides_of(direction).filter(|_| direction.is_some() || holds) {
+            streak(&mut self.0[own.side()], holds);
         }
     }
 
@@ -172,6 +173,11 @@ fn follow<T>(last: &mut Option<(T, u32)>, now: Option<T>) {
     *last = now.map(|now| (now, before.saturating_add(1)));
 }
 
+/// The directions that a throw may have.
+fn sides_of(direction: Option<Direction>) -> impl Iterator<Item = Direction> {
+    Direction::BOTH.into_iter().filter(move |own| direction.is_none_or(|direction| direction == *own))
+}
+
 /// A time in seconds since 1970, in half the memory of a [`Timestamp`].
 pub(super) fn unix_s(at: Timestamp) -> u32 {
     u32::try_from(at.as_second().clamp(0, u32::MAX.into())).unwrap_or_default()
@@ -201,8 +207,8 @@ impl Operation {
         }
         let [of_machine, own] = [None, direction].map(|of| self.incomplete_in_a_row.of(of));
         let (in_a_row, in_direction) = (of_machine.max(own), direction.filter(|_| own > of_machine));
-        if let Some(direction) = direction {
-            let own = &mut self.sides[direction.side()];
+        for own in sides_of(direction) {
+            let own = &mut self.sides[own.side()];
             match &observation.outcome {
                 Some(Err(rejection)) => own.rejected = Some(rejection.code().to_owned()),
                 Some(Ok(_)) => {}
@@ -291,7 +297,7 @@ impl Operation {
         if evaluated {
             self.blind_in_a_row.count(direction, blind.is_some());
         }
-        for own in Direction::BOTH.into_iter().filter(|own| direction.is_none_or(|direction| direction == *own)) {
+        for own in sides_of(direction) {
             let own = &mut self.sides[own.side()];
             own.rejections = own.rejections << 1 | u32::from(!evaluated);
         }

@@ -28,6 +28,11 @@ impl<T, const N: usize> LastValues<T, N> {
         oldest
     }
 
+    /// Removes and returns the value at `index`.
+    pub(crate) fn remove(&mut self, index: usize) -> T {
+        self.0.remove(index)
+    }
+
     /// Removes all values, and frees their memory.
     pub(crate) fn clear(&mut self) {
         *self = Self::default();

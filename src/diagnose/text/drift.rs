@@ -5,7 +5,7 @@ use crate::{
     diagnose::{
         Cause, RunnerUp, SensorChannel,
         drift::{
-            Attribution, Awaited, CLOSE, DECISIVE, Explanation, HEALTHY_BELOW, IntermittentFault, LimitForecast,
+            Attribution, Awaited, CLOSE, DECISIVE, Explanation, HEALTHY_BELOW, IntermittentFault, Left, LimitForecast,
             Naming, Rival,
         },
         statistics::percent,
@@ -130,13 +130,18 @@ pub(crate) fn intermittent_unknown(name: &str, cause: Cause) -> String {
     )
 }
 
-/// Text of a drift that has ended; `left`: the present size in either sense, as part of the limit; `rise`: whether it
-/// was a rise.
-pub(crate) fn cleared(name: &str, cause: Cause, left: f64, rise: bool) -> String {
-    let state = if left >= 1.0 {
+/// Text of a drift that has ended, with the size that is `left`; `rise`: whether it was a rise.
+pub(crate) fn cleared(name: &str, cause: Cause, left: Left, rise: bool) -> String {
+    let change = match cause {
+        Cause::Unattributed => "the reported change".to_owned(),
+        _ => format!("the change of {cause}"),
+    };
+    let state = if left.in_sense >= 1.0 {
+        format!("Machine {name}: {change} is no longer certain: the last throws scatter too much to show it.")
+    } else if left.size >= 1.0 {
         format!("Machine {name}: {cause} has now changed in the opposite sense.")
-    } else if left >= HEALTHY_BELOW {
-        format!("Machine {name}: {cause} is below its warning limit again.")
+    } else if left.size >= HEALTHY_BELOW {
+        format!("Machine {name}: {change} is below its warning limit again.")
     } else {
         back_to_normal(name, cause)
     };

@@ -168,13 +168,18 @@ pub(crate) fn start(name: &str, [delay, gain, running]: [Level; 3], throws: usiz
     let more = if gain.value < 0.0 { "less" } else { "more" };
     format!(
         "Machine {name}: the start of the movement has changed, over {throws} throws: {moves} after the start \
-         of the current, and accelerates {:.0} % (±{:.0} %) {more}, as fitted over its first millimetres. The running current ({:+.0} %) does not explain \
+         of the current, and accelerates {:.0} % (±{:.0} %) {more}, as fitted over its first millimetres. The running current ({} %) does not explain \
          this, so no running part is named. Check the brake, which may release late, play and lost motion in drive \
          and rods, and whether the position sensor is loose or its values are late. Then look for added load.",
         gain.pct().abs(),
         gain.half_width_pct(),
-        running.pct()
+        signed(running.pct())
     )
+}
+
+/// A whole number with its sign; zero has "+".
+fn signed(value: f64) -> String {
+    format!("{:+.0}", value.round() + 0.0)
 }
 
 /// Text for a current at the end of the stroke that has changed, over `throws` throws of a direction; `changes`: a part
@@ -239,10 +244,10 @@ pub(crate) fn runs_on(name: &str, count: u32, longest_s: f64, usual_s: f64) -> S
 pub(crate) fn end_change(direction: Direction, expected_a: f64, rise_a: Level, running: f64) -> String {
     let pct = if expected_a > 0.0 { format!(" ({:+.0} %)", 100.0 * rise_a.value / expected_a) } else { String::new() };
     format!(
-        "{direction} from {expected_a:.2} to {:.2} A (±{:.2} A){pct}, with a running current of {:+.0} %",
+        "{direction} from {expected_a:.2} to {:.2} A (±{:.2} A){pct}, while the running current changed by {} %",
         expected_a + rise_a.value,
         1.96 * rise_a.sd,
-        percent(running)
+        signed(percent(running))
     )
 }
 
