@@ -154,6 +154,11 @@ impl Observation {
         self.has_features_only() || self.estimate().is_some_and(|estimate| estimate.grade == Grade::CurrentOnly)
     }
 
+    /// Whether the throw has coefficients, or the features of a throw without them.
+    pub(super) fn has_result(&self) -> bool {
+        self.estimate().is_some() || self.is_current_only()
+    }
+
     /// Whether the throw has no toe position. That of a three-phase motor may have one.
     pub(super) fn is_without_position(&self) -> bool {
         self.is_current_only() && self.features.travel_mm.is_none()

@@ -438,3 +438,25 @@ fn a_new_baseline_in_the_future_does_not_make_throws_outdated() {
     machine.monitor.tick(now, &settings);
     assert!(!dated(&mut machine.monitor, 2));
 }
+
+/// The motor runs on after the arrival of the toe, so a throw with a position seems shorter than one without.
+#[test]
+fn a_toe_sensor_that_is_fitted_later_starts_a_new_baseline() {
+    for stroke_mm in [None, Some(115.0)] {
+        let mut drive = Drive::new(79_900, Voltage::Published);
+        (drive.has_toe_sensor, drive.stroke_mm, drive.push_s) = (false, stroke_mm, 0.12);
+        drive.stay_healthy(130, State::SOUND);
+        let mut started = Vec::new();
+        for throw in 0..160 {
+            // Throw 10 comes from another machine.
+            drive.has_toe_sensor = throw == 10 || throw >= 20;
+            let observation = drive.throw(State::SOUND);
+            started.extend(drive.monitor.fitted(&observation).map(|_| throw));
+            assert_eq!(drive.observe(&observation).events, [], "throw {throw}, stroke {stroke_mm:?}");
+        }
+        assert_eq!(started, [24], "stroke {stroke_mm:?}");
+        assert_eq!(drive.monitor.state(), MachineState::Healthy);
+        let events = drive.events(40, State { friction: 1.5, ..State::SOUND });
+        assert!(events.iter().any(|event| event.cause == Cause::Friction), "{events:#?}");
+    }
+}

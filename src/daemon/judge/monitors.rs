@@ -206,7 +206,8 @@ impl Monitors {
         observation.started_at = dated.at;
         let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
         let monitor = self.monitor(&stored.machine);
-        let command = monitor.configured(parameters, observation.started_at).or(boot.command);
+        let fitted = if dated.is_outdated { None } else { monitor.fitted(&observation) };
+        let command = monitor.configured(parameters, observation.started_at).or(boot.command).or(fitted);
         if let Some(Command::Rebaseline { why, .. }) = &command {
             tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
         }

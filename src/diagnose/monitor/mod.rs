@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    AlarmEvent, Away, Blindness, Cause, Drifting, MachineState, Parameters, Present, Settings, Severity,
+    AlarmEvent, Away, Blindness, Cause, Drifting, MachineState, Observation, Parameters, Present, Settings, Severity,
     alarm::{Actor, Alarms, Command, CommandError, Maintenance, Rule, Step},
     baseline::{BaselineRecord, Neutral},
     drift::{DriftAlarms, Instruments},
@@ -51,6 +51,10 @@ pub struct MachineMonitor {
     in_service_since: Option<Timestamp>,
     /// Whether a throw with a toe position was observed since the last rebaseline.
     has_position: bool,
+    /// Whether a throw without one was observed since then.
+    had_no_position: bool,
+    /// Consecutive throws with a toe position of a machine whose throws had none.
+    fitted: u8,
     /// Parameters of the last identified throw.
     parameters: Option<Parameters>,
     /// The stored snapshot that this program could not read.
@@ -68,6 +72,10 @@ impl Default for Version {
         Self(2)
     }
 }
+
+/// Consecutive throws with a toe position that start a new baseline of a machine without one: a single one may be that
+/// of another machine.
+const FITTED_IN_A_ROW: u8 = 5;
 
 impl MachineMonitor {
     /// A monitor without throws; `name` is the name of the machine in texts.
@@ -194,12 +202,31 @@ impl MachineMonitor {
         self.parameters = Some(parameters.with_last_stroke(before));
         let changed = before?.changed(&parameters, self.has_position)?;
         let why = format!("the configuration of the machine changed: {changed}");
-        let by = "pointsd".to_owned();
         let now = to_micros(now);
         // Earlier throws are estimated with the new parameters too, so they count: `in_service_since` stays.
         self.forget_boots(now);
+        Some(self.rebaseline_by_itself(why, now))
+    }
+
+    /// Counts the throws with a toe position of a machine whose throws had none. Their durations end with the arrival of
+    /// the toe, and not with the motor, so they cannot be compared with earlier ones: after [`FITTED_IN_A_ROW`] of them
+    /// a new baseline starts. Returns the command that does this. Call it before the throw is observed.
+    pub fn fitted(&mut self, throw: &Observation) -> Option<Command> {
+        if self.maintenance.is_some() || !throw.has_result() {
+            return None;
+        }
+        self.fitted = if self.has_new_position(throw) { self.fitted.saturating_add(1) } else { 0 };
+        (self.fitted >= FITTED_IN_A_ROW).then(|| {
+            let why = "the throws have a toe position (position_mm) now, and had none before".to_owned();
+            self.rebaseline_by_itself(why, to_micros(throw.started_at))
+        })
+    }
+
+    /// Starts a new baseline, as the throws cannot be compared with the present one; returns the command that does this.
+    fn rebaseline_by_itself(&mut self, why: String, now: Timestamp) -> Command {
+        let by = "pointsd".to_owned();
         self.rebaseline(&by, &why, Actor { by: Some(&by), why: Some(&why) }, now);
-        Some(Command::Rebaseline { by, why })
+        Command::Rebaseline { by, why }
     }
 
     /// Removes and returns the events since the last verdict, as those of [`Self::date`].
@@ -263,7 +290,7 @@ impl MachineMonitor {
         self.drift.conditions = Default::default();
         self.operation.forget_normal();
         self.thermometer = Thermometer::default();
-        self.has_position = false;
+        (self.has_position, self.had_no_position, self.fitted) = (false, false, 0);
         self.tracks = Tracks::default();
         self.neutral = Neutral::default();
         self.instruments = Instruments::default();

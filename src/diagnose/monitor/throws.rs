@@ -92,11 +92,14 @@ impl MachineMonitor {
         let step = &mut Step { alarms: &mut alarms, name: &name, at, throw: Some(&observation.throw), settings };
         // A machine that lost its toe sensor cannot be compared with its baseline.
         let without_position = self.has_lost_position(observation);
-        let has_result = observation.estimate().is_some() || observation.is_current_only();
-        self.has_position |= has_result && !observation.is_without_position();
+        if observation.has_result() {
+            let is_without = observation.is_without_position();
+            self.has_position |= !is_without && !self.had_no_position;
+            self.had_no_position |= is_without;
+        }
         self.learn_neutral(observation);
         let mut evaluated = Evaluated::of(observation)
-            .filter(|_| !without_position)
+            .filter(|_| !self.differs_in_position(observation))
             .map(|throw| self.neutral.corrected(throw))
             .map(|throw| match self.instruments.gauges.shift(throw.direction, features) {
                 Some(shift) => throw.without_shift(shift),
@@ -182,6 +185,18 @@ impl MachineMonitor {
         self.has_position && observation.is_without_position()
     }
 
+    /// Whether the throw has a toe position, and the earlier throws of the machine had none.
+    pub(super) fn has_new_position(&self, observation: &Observation) -> bool {
+        let is_known_without = self.had_no_position && !self.has_position;
+        is_known_without && observation.has_result() && !observation.is_without_position()
+    }
+
+    /// Whether only the throw or only its baseline has a toe position. Without one, the duration ends with the motor,
+    /// which often runs on after the arrival of the toe.
+    fn differs_in_position(&self, observation: &Observation) -> bool {
+        self.has_lost_position(observation) || self.has_new_position(observation)
+    }
+
     /// The verdict on a throw without effect: the present of the machine.
     fn verdict(&self, observation: &Observation, settings: &Settings) -> Verdict {
         let baseline = observation.direction.and_then(|direction| {
@@ -250,7 +265,7 @@ impl MachineMonitor {
         if observation.unusual_run_s.is_none() {
             self.operation.on_evaluation(is_monitored, observation, self.blind.as_ref(), step);
         }
-        let is_comparable = observation.covers_stroke() && !self.has_lost_position(observation);
+        let is_comparable = observation.covers_stroke() && !self.differs_in_position(observation);
         if let (Some(direction), Some(duration_s), true) = (direction, features.duration_s, is_comparable)
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {
@@ -273,7 +288,7 @@ impl MachineMonitor {
         let without_position = observation.is_without_position();
         let is_usable = observation.is_whole() && observation.faulty_sensor().is_none();
         let Some(direction) = observation.direction.filter(|_| is_usable) else { return false };
-        let features = if self.has_lost_position(observation) {
+        let features = if self.differs_in_position(observation) {
             without_duration(all)
         } else if observation.is_current_only() {
             all.clone()
@@ -307,7 +322,7 @@ impl MachineMonitor {
         }
         let Some(direction) = observation.direction.filter(|_| observation.is_whole()) else { return false };
         let timed = &observation.features;
-        let untimed = self.has_lost_position(observation).then(|| without_duration(timed));
+        let untimed = self.differs_in_position(observation).then(|| without_duration(timed));
         let features = (untimed.as_ref().unwrap_or(timed), observation.temperature_c);
         let found = self.features.on_features(direction, features, &self.instruments.gauges, step);
         // How much a known resistance slows a series-wound motor is unknown, so its alarm explains the features.
@@ -392,9 +407,8 @@ impl MachineMonitor {
     }
 }
 
-/// The features of a throw without the toe position that earlier throws had. Its duration ends with the motor, which
-/// often runs on after the arrival of the toe, and not with this arrival, so it cannot be compared. The back-EMF is
-/// from the duration.
+/// The features of a throw that [differs in its position](MachineMonitor::differs_in_position) from earlier ones: its
+/// duration, and the back-EMF, which is from it, cannot be compared.
 fn without_duration(all: &Features) -> Features {
     Features { duration_s: None, back_emf_v_s_per_rad: None, ..all.clone() }
 }

@@ -6,7 +6,7 @@ use statrs::function::erf::erf;
 
 use super::{
     movement::{INRUSH_S, MIN_QUIET, Movement},
-    samples::{every, quantum, samples_in},
+    samples::{every, quantum, samples_in, second_difference_noise},
 };
 use crate::{
     estimate::{lanes::largest, rejection::Rejection},
@@ -24,6 +24,10 @@ const CLIPPED_SHARE: f64 = 0.5;
 /// one step within the plateau, so one width outside it has fallen by nine steps at most.
 const CLIPPED_SAMPLES: usize = 3;
 const CLIPPED_FLANK: f64 = 30.0;
+/// Probability above which noise may have made the samples of a plateau equal. Under them, the crest then varies by this
+/// many standard deviations of the noise more.
+const EQUAL_CHANCE: f64 = 1e-6;
+const CREST_SIGMAS: f64 = 4.0;
 /// Least number of equal consecutive samples of a stuck channel.
 const REPEATED_SAMPLES: f64 = 25.0;
 /// Probability, at each sample, that a working channel counts as stuck. A throw at 20 kHz has 90,000 samples.
@@ -77,7 +81,10 @@ pub(crate) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
         let drop_at = |k: usize| current.get(k).map_or(0.0, |i| limit - sign * i);
         let before = drop_at(from.saturating_sub(length));
         let after = drop_at(from + 2 * length - 1);
-        let steep = CLIPPED_FLANK * quantum(current);
+        let step = quantum(current);
+        let noise = second_difference_noise(current, &mut Vec::new());
+        let by_chance = equal_share(noise / step).powf(length as f64) > EQUAL_CHANCE;
+        let steep = CLIPPED_FLANK * if by_chance { step + CREST_SIGMAS * noise } else { step };
         if before.min(after).max(drop_at(from - 1)) > steep && before > steep {
             return Err(Rejection::Clipped { limit: sign * limit, at_s: from as f64 * interval_s });
         }
@@ -135,12 +142,15 @@ pub(crate) fn sticking(
     Ok(())
 }
 
-/// Largest number of equal consecutive samples of a working channel with this noise \[steps of the converter\], for the
-/// worst case: a level in the middle of a converter step. White noise then leaves the value within the step with the
-/// probability erf(1 / (2 √2 noise)).
+/// Largest number of equal consecutive samples of a working channel with this noise \[steps of the converter\].
 fn repeated_by_chance(noise: f64) -> f64 {
-    let same = erf(0.5 * FRAC_1_SQRT_2 / noise);
-    REPEATED_SAMPLES.max(REPEATED_CHANCE.ln() / same.ln())
+    REPEATED_SAMPLES.max(REPEATED_CHANCE.ln() / equal_share(noise).ln())
+}
+
+/// Probability that white noise \[steps of the converter\] leaves a sample within a converter step, for the worst case:
+/// a level in the middle of the step.
+fn equal_share(noise: f64) -> f64 {
+    erf(0.5 * FRAC_1_SQRT_2 / noise)
 }
 
 /// Largest number of equal consecutive samples of a working channel that repeats its values as at rest. A logger that
@@ -337,6 +347,23 @@ mod tests {
 
     use super::*;
     use crate::estimate::trace::samples::Level;
+
+    /// A crest as that of an inrush at 1 kHz, with a noise of two converter steps, or clipped at three quarters.
+    #[test]
+    fn equal_samples_of_a_noisy_crest_are_not_clipped() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut false_alarms = 0;
+        for _ in 0..20_000 {
+            let crest = |k: i32| 25.8 / (1.0 + (f64::from(k) / 25.0).powi(2));
+            let mut samples: Vec<f64> = (-100..300)
+                .map(|k| 0.01 * (100.0 * crest(k) + 2.0 * rng.sample::<f64, _>(StandardNormal)).round())
+                .collect();
+            false_alarms += u32::from(clipping(&samples, 1e-3).is_err());
+            samples.iter_mut().for_each(|i| *i = i.min(19.0));
+            assert!(matches!(clipping(&samples, 1e-3), Err(Rejection::Clipped { .. })));
+        }
+        assert_eq!(false_alarms, 0);
+    }
 
     /// The level is in the middle of a converter step, where equal samples are most frequent.
     #[test]
