@@ -200,9 +200,16 @@ impl Attribution {
         let (least_sd, least_part) = if is_spring { OPPOSITE_SPRING } else { OPPOSITE };
         let is_shown =
             |part: &Explanation| part.size.abs() > least_sd * part.size_sd && part.relevance(settings) > least_part;
+        let explains = |window: &Window| {
+            let score = |cause| window.fit([cause], settings).score;
+            let others = Cause::PHYSICAL.into_iter().filter(|other| window.shows(*other)).map(score);
+            score(cause) <= others.fold(f64::INFINITY, f64::min) + CLOSE
+        };
         let opposite = |[normal, reverse]: &[Option<Window>; 2]| {
-            let parts = [normal.as_ref()?, reverse.as_ref()?].map(|window| window.single(cause, settings));
-            (parts[0].size * parts[1].size < 0.0 && parts.iter().all(is_shown)).then_some(parts)
+            let windows = [normal.as_ref()?, reverse.as_ref()?];
+            let parts = windows.map(|window| window.single(cause, settings));
+            let is_opposite = parts[0].size * parts[1].size < 0.0 && parts.iter().all(is_shown);
+            (is_opposite && windows.into_iter().all(explains)).then_some(parts)
         };
         match opposite(levels).or_else(|| opposite(last_few).filter(|_| is_spring)) {
             Some(parts) => Self { naming: Naming::Opposite(parts), rival: None, runner_up: None, lead: 0.0, ..self },

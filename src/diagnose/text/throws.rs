@@ -134,6 +134,9 @@ pub(crate) fn features(
         && load.is_some_and(|load| load < -LEAST_FALL);
     let check = if travel.is_some_and(|travel| travel > 0.0) {
         "The rails cannot move beyond the stock rail: check the position sensor, its gain and the adjustment of the stroke."
+    } else if travel.is_some() && duration.is_none_or(|duration| duration > 0.0) {
+        "The toe seems to stop earlier, but the throws do not end sooner: check whether the points close, then the \
+         position sensor, its gain and the adjustment of the stroke."
     } else if duration.is_some_and(|duration| duration < 0.0) && !is_easier {
         "The throws end sooner: check at once whether the points close and lock. Then check limit switches, adjustment of \
          the stroke, overload protection and clutch, a higher supply voltage, weaker magnets, and the logger's sampling \
