@@ -134,8 +134,10 @@ impl Observation {
     /// Whether the recording has a whole throw, which the points completed. If it begins or ends during the movement,
     /// or the movement began with an open toe, duration and charge are lower bounds.
     pub(super) fn is_whole(&self) -> bool {
-        let is_cut_off =
-            matches!(self.rejection(), Some(Rejection::StartMissing { .. } | Rejection::EndMissing { .. }));
+        let is_cut_off = matches!(
+            self.rejection(),
+            Some(Rejection::StartMissing { .. } | Rejection::MovedBeforeCurrent { .. } | Rejection::EndMissing { .. })
+        );
         self.covers_stroke() && !is_cut_off
     }
 

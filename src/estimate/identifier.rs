@@ -320,6 +320,7 @@ fn identify_current(
         .and_then(|()| missing::within(trace, start_s - movement.interval_s, start_s + INRUSH_S).map_or(Ok(()), Err))
         .and_then(|()| usable(movement, settings))
         .and_then(|()| too_slow.map_or(Ok(()), Err))
+        .and_then(|()| completeness::begins_at_rest(movement, scratch))
         .and_then(|()| {
             let known = current_only::known(movement, throw, settings);
             // Without samples at rest the noise is that of differences, and in a slow recording these are the ripple.
@@ -371,6 +372,7 @@ fn reliable(features: Features, outcome: &Result<Estimate, Rejection>) -> Featur
         // Without a motor there is no time from its start.
         Err(Rejection::NoCurrent { .. }) => features.without(Channel::Current).without_times(),
         Err(Rejection::TooSlow { .. }) => features.without_times(),
+        Err(reason) if reason.never_arrived() => Features { duration_s: None, release_s: None, ..features },
         _ => features,
     }
 }
@@ -386,7 +388,7 @@ fn features_of(
     add_supply(&mut features, throw);
     let is_damaged = outcome.as_ref().is_err_and(|reason| {
         let is_false = matches!(reason, Rejection::PositionJump { .. } | Rejection::TooSlow { .. });
-        is_false || reason.faulty_channel().is_some()
+        is_false || reason.never_arrived() || reason.faulty_channel().is_some()
     });
     if !is_damaged
         && settings.motor != Motor::ThreePhase

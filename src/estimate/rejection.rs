@@ -66,7 +66,7 @@ pub enum Rejection {
     NoCurrent { travel_mm: f64 },
     /// The toe moved before the motor was on.
     #[error(
-        "the toe moved {moved_mm:.2} mm before the current rose: the channels are not synchronous, or the recording begins with the end of an earlier movement"
+        "the toe moved {moved_mm:.2} mm before the current rose: the recording begins during a movement, or the channels are not synchronous"
     )]
     MovedBeforeCurrent { moved_mm: f64 },
     /// The recording began after the start of the motor, or its first samples are lost.
@@ -284,6 +284,11 @@ impl Rejection {
             Self::NoCurrent { .. } | Self::Clipped { .. } => Some(Channel::Current),
             _ => None,
         }
+    }
+
+    /// Whether the toe is at its start when the motor stops, so that its movement has no duration.
+    pub(crate) fn never_arrived(&self) -> bool {
+        matches!(self, Self::NoMovement | Self::MovedBackwards { returned: true, .. })
     }
 
     /// Whether the points did not complete their movement, which is a fault of the machine and not of the sensors.

@@ -11,7 +11,7 @@ use pointsd::{
 };
 
 use crate::{
-    drive::{Drive, State, Voltage, with_positions},
+    drive::{Drive, State, Voltage, with_positions, with_trace},
     fleet::channels,
     operational::{ended, feed, machine, raised, summary},
 };
@@ -458,5 +458,26 @@ fn a_toe_sensor_that_is_fitted_later_starts_a_new_baseline() {
         assert_eq!(drive.monitor.state(), MachineState::Healthy);
         let events = drive.events(40, State { friction: 1.5, ..State::SOUND });
         assert!(events.iter().any(|event| event.cause == Cause::Friction), "{events:#?}");
+    }
+}
+
+/// Duration, current and charge of such a recording are those of a part of the throw.
+#[test]
+fn a_recording_that_begins_after_the_inrush_shows_nothing_about_the_points() {
+    for (voltage, stroke_mm) in [(Voltage::Unknown, None), (Voltage::Published, Some(115.0))] {
+        let mut drive = Drive::new(79_950, voltage);
+        drive.stroke_mm = stroke_mm;
+        drive.stay_healthy(120, State::SOUND);
+        drive.logger = |throw| {
+            with_trace(throw, |rate_hz, current, position| {
+                #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0.4 s of samples")]
+                let from = (0.4 * rate_hz) as usize;
+                (rate_hz, current[from..].to_vec(), position[from..].to_vec())
+            })
+        };
+        let events = drive.events(40, State::SOUND);
+        let [event] = &events[..] else { panic!("{voltage:?}: {events:#?}") };
+        assert_eq!(event.cause, Cause::NotMonitored, "{}", event.text);
+        assert!(event.text.contains("before the motor starts"), "{}", event.text);
     }
 }

@@ -213,6 +213,11 @@ const TABLE: &[Damage] = &[
     ("2 mm of noise in the position", "noisy", |c| c.noise_in_position(2.0)),
     ("6 mm of noise in the position", "noisy", |c| c.noise_in_position(6.0)),
     ("20 mm of noise in the position", "noisy", |c| c.noise_in_position(20.0)),
+    ("45 mm of noise in the position", "noisy", |c| c.noise_in_position(45.0)),
+    ("an open input in place of the position", "noisy", |c| {
+        let mut noise = ChaCha8Rng::seed_from_u64(4);
+        c.position.iter_mut().for_each(|x| *x = 115.0 * noise.random::<f64>());
+    }),
     ("hum of 6 mm in the position", "noisy", |c| {
         for (k, x) in c.position.iter_mut().enumerate() {
             *x += 6.0 * (std::f64::consts::TAU * 0.05 * k as f64).sin();

@@ -22,8 +22,9 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
         Some(RejectionCode::Undersampled) => {
             "the sampling rate of the logger, and set anti_alias_hz if it has a filter"
         }
-        Some(RejectionCode::StartMissing | RejectionCode::OnsetMissing) => {
-            "that the logger records some tenths of a second before the motor starts"
+        Some(RejectionCode::StartMissing | RejectionCode::OnsetMissing | RejectionCode::MovedBeforeCurrent) => {
+            "that the logger records some tenths of a second before the motor starts, and that current and position are of \
+             the same moment"
         }
         Some(RejectionCode::EndMissing) => {
             "that the logger records until the motor is off, and whether the machine became slow"

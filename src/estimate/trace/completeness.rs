@@ -3,7 +3,7 @@
 use super::{
     damage::LEAST_SLIP,
     movement::{LARGEST_POSITION_SHARE, LATE_START_SHARE, MIN_QUIET, Movement, has_decayed},
-    samples::{Level, SD_PER_MEDIAN, every, first_difference_noise, mean, median_distance, peak},
+    samples::{Level, SD_PER_MEDIAN, every, first_difference_noise, mean, median_distance, median_of, peak},
 };
 use crate::{
     estimate::{rejection::Rejection, settings::Settings},
@@ -96,7 +96,9 @@ pub(crate) fn course(movement: &Movement<'_>, settings: &Settings, scratch: &mut
     let least =
         LEAST_TRAVEL_MM.max(LEAST_TRAVEL_SHARE * settings.stroke_mm.unwrap_or(0.0)).max(LEAST_TRAVEL_SIGMAS * noise_mm);
     if travel_mm.max(furthest) < least {
-        return Err(if travel_mm > LARGEST_BEND_MM.max(MEDIAN_SIGMAS * noise_mm) {
+        // In noise that may hide a whole stroke, nothing shows that the toe stood still.
+        let hides_stroke = LEAST_TRAVEL_SIGMAS * noise_mm > settings.stroke_mm.unwrap_or(USUAL_STROKES_MM.0);
+        return Err(if hides_stroke || travel_mm > LARGEST_BEND_MM.max(MEDIAN_SIGMAS * noise_mm) {
             noisy
         } else {
             Rejection::NoMovement
@@ -170,6 +172,17 @@ pub(crate) fn motor_start(movement: &Movement<'_>) -> Result<(), Rejection> {
     let first_a = movement.current_a[0] - movement.current.mean;
     let is_late = movement.quiet < MIN_QUIET && first_a.abs() > LATE_START_SHARE * movement.peak_a;
     if is_late { Err(Rejection::StartMissing { current_a: first_a }) } else { Ok(()) }
+}
+
+/// Rejects a recording that begins after the inrush, while the motor runs: its current is larger at the beginning than
+/// at the end, and does not decay.
+pub(crate) fn begins_at_rest(movement: &Movement<'_>, scratch: &mut Vec<f64>) -> Result<(), Rejection> {
+    let current = movement.current_a;
+    let few = current.len().min(5);
+    let [lead, tail] = [&current[..few], &current[current.len() - few..]].map(|part| median_of(part, scratch));
+    let is_running = lead.abs() > tail.abs() && (lead - tail).abs() > LATE_START_SHARE * peak(current, tail);
+    let is_inrush = movement.quiet < MIN_QUIET || has_decayed(lead, current, tail, movement.interval_s);
+    if is_running && !is_inrush { Err(Rejection::StartMissing { current_a: lead - tail }) } else { Ok(()) }
 }
 
 /// Whether the position is in metres: the travel is a thousandth of a stroke, and finely resolved. The travel of a
