@@ -21,8 +21,8 @@ use crate::{
 /// and noise, shows the share of faults named right and the delay in throws. The rule of the paper and a CUSUM are
 /// scored on the same throws.
 ///
-/// The same seed gives the same report, on any computer and with any number of threads. In a release build a full run
-/// takes more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not
+/// The same seed gives the same report with any number of threads. In a release build a full run takes more than half
+/// an hour on two cores, `--quick` some ten minutes. Exit codes: 0 all goals met; 1 some goals not
 /// met, each named on stderr; 64 --out is no .svg or .html; 73 the file of --out cannot be created.
 #[derive(Debug, Args)]
 #[command(

@@ -194,7 +194,12 @@ fn text(found: &Identification, estimate: &Estimate, reason: Option<&str>) -> St
         row("a1/b0", ratios[0], ratios_sd[0], "A s/rad"),
         row("a0/b0", ratios[1], ratios_sd[1], "A/rad"),
         "± is the half width of the 95 % interval\n".to_owned(),
-        estimate.fit.map(|fit| format!("fit {:.4} % in {} iterations, ", fit.pct, fit.iterations)).unwrap_or_default(),
+        // That of the ratios is unknown: `fit` is of the model that was not accepted.
+        estimate
+            .fit
+            .filter(|_| !estimate.ratios_only)
+            .map(|fit| format!("fit {:.4} % in {} iterations, ", fit.pct, fit.iterations))
+            .unwrap_or_default(),
         format!("from {:.3} s to {:.3} s\n", estimate.start_s, estimate.end_s),
         features_text(found),
     ]

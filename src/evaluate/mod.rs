@@ -44,8 +44,8 @@
 //!
 //! **Healthy** machines: every alarm is false. Further fleets have scatter or weather that the diagnosis does not
 //! assume, and no goals: strong serial correlation; heavy tails (Student's t with 3 degrees of freedom); three times
-//! the usual scatter; a year with a temperature swing of 20 K up and down, not published; wet spells of 15 throws with
-//! 20 % less friction, once in 20 days.
+//! the usual scatter; 200 days of a year with a temperature swing of 20 K up and down, not published; wet spells of 15
+//! throws with 20 % less friction, once in 20 days.
 //!
 //! **Budget**: with warning limits near 0, only the false-alarm budget of the drift rule prevents alarms. Lives end at
 //! their first alarm, so the rate is alarms per throw.

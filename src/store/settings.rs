@@ -19,7 +19,7 @@ settings! {
         /// The database file. Its folder must be writable: SQLite keeps `-wal` and `-shm` files beside it.
         pub path: PathBuf = PathBuf::from("points.db");
         /// Largest size of the data \[MiB\], 16 to 1,048,576. Above it the oldest traces are dropped first, then the
-        /// oldest throws with their estimates, last alarms.
+        /// oldest judged throws with their estimates, then the oldest pending throws, last alarms.
         pub max_size_mib: u64 = 4096, Within(16.0, f64::from(1 << 20), "MiB");
         /// Largest number of traces, 100 to 100,000,000.
         pub max_traces: u64 = 200_000, Within(100.0, 1e8, "traces");

@@ -26,7 +26,8 @@ impl Store {
             DiskLevel::Full => Some((Severity::Critical, "its disk is full, and writes fail. Free some space now")),
             DiskLevel::Failing => Some((
                 Severity::Critical,
-                "writing to its disk fails, and received throws cannot be stored. Check the disk",
+                "writing to its database fails, and received throws wait. Check whether another program holds a lock of the \
+                 file, then the disk",
             )),
         };
         let disk = disk.map(|(severity, text)| (severity, text.to_owned()));

@@ -267,3 +267,33 @@ async fn empty_boots_are_deleted_also_behind_those_of_many_quiet_machines() {
     assert_eq!(query::<(i64,)>(&store, loud).await, [(1_001,)]);
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM boot").await, [(2_501,)]);
 }
+
+/// The next throws fill the gap before the wrong number. With the number deleted, they must not count as deleted too.
+#[tokio::test]
+async fn a_deleted_throw_with_a_wrong_number_makes_no_later_throw_a_duplicate() {
+    let (_folder, store) = fresh_with(|settings| Settings { max_throws: 100, ..settings }).await;
+    for throw_no in (1..=50).chain([900_000]).chain(51..=160) {
+        judged_at(&store, throw_no, at(60 * i64::try_from(throw_no).unwrap())).await;
+    }
+    let done = store.keep_bounds(Some(at(0))).await.unwrap();
+    assert_eq!(done[&Dropped::Throws], 61);
+    judged(&store, 161, 165).await;
+    let again = store.spool(&machine("21B"), &throw("b1", 7), at(0)).await.unwrap();
+    assert_eq!(again, Spooled::Duplicate);
+}
+
+#[tokio::test]
+async fn a_counter_that_restarts_below_the_deleted_numbers_makes_no_duplicates() {
+    let (_folder, store) = fresh_with(|settings| Settings { max_throws: 100, ..settings }).await;
+    judged(&store, 1, 200).await;
+    store.keep_bounds(Some(at(0))).await.unwrap();
+    for throw_no in 1..=3 {
+        let mut later = throw("b1", throw_no);
+        later.started_at += SignedDuration::from_hours(24 * 365);
+        let answer = store.spool(&machine("21B"), &later, at(20_000)).await.unwrap();
+        assert!(matches!(answer, Spooled::New(_)), "{throw_no}: {answer:?}");
+        let again = store.spool(&machine("21B"), &later, at(20_000)).await.unwrap();
+        assert_eq!(again, Spooled::Duplicate);
+    }
+    assert_eq!(store.statistics().await.unwrap().counters()["contradicted_throws"], 3);
+}

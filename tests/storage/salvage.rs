@@ -266,6 +266,8 @@ async fn with_little_space_the_boots_are_kept_without_their_throws() {
     assert_eq!((salvaged.saved("monitor"), salvaged.saved("alarm"), salvaged.saved("throw")), (10, 10, 0));
     let boots = "SELECT boot_row, highest_no FROM boot ORDER BY boot_row LIMIT 2";
     assert_eq!(query::<(i64, i64)>(&store, boots).await, [(1, 21_000), (2, 100)]);
+    let said = salvaged.text();
+    assert!(said.contains("Its throws, estimates and traces were not copied"), "{said}");
 }
 
 /// Without space for a copy of the broken file, an empty database would hide its baselines for ever.

@@ -1,7 +1,8 @@
 //! Opening of the database: creation, check, recovery of a broken file, migration.
 //!
-//! The daemon must start with any file. A broken file is renamed, never deleted, and a new database replaces it; the
-//! daemon raises an alarm from the report.
+//! The daemon starts with a broken file: it is renamed, never deleted, and a new database replaces it. The alarm about it
+//! lasts while the renamed file is there. The daemon does not start with the database of another program or of a newer
+//! version, nor without space for the new database.
 
 use std::{
     fs::File,

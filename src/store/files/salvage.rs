@@ -86,8 +86,9 @@ static TABLES: [Table; 15] = [
 ];
 
 /// The tables that are copied. If there is no space for them, a smaller extent is tried.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) enum Extent {
+    #[default]
     All,
     WithoutTraces,
     /// The tables that the diagnosis needs, and the boots, without which the backlogs would be fetched again.
@@ -160,6 +161,8 @@ pub struct Salvaged {
     pub rows: BTreeMap<&'static str, u64>,
     /// Number of unreadable rows of each table; for a table without readable rows, its whole range of keys.
     pub lost: BTreeMap<&'static str, u64>,
+    /// The tables that were copied.
+    extent: Extent,
 }
 
 impl Salvaged {
@@ -193,7 +196,15 @@ impl Salvaged {
             part("trace", "traces"),
         ];
         let saved: Vec<String> = parts.into_iter().flatten().collect();
-        format!("what could be read is in the new one: {}", saved.join(", "))
+        let left_out = match self.extent {
+            Extent::All => "",
+            Extent::WithoutTraces => ". Its traces were not copied, as there is too little space",
+            Extent::Diagnosis => {
+                ". Its throws, estimates and traces were not copied, as there is too little space. Throws that were not \
+                 judged yet are among them"
+            }
+        };
+        format!("what could be read is in the new one: {}{left_out}", saved.join(", "))
     }
 }
 
@@ -229,7 +240,7 @@ pub(super) async fn salvage(
 
 /// Copies the readable rows of the attached database.
 async fn copy_tables(connection: &mut SqliteConnection, extent: Extent) -> sqlx::Result<Salvaged> {
-    let mut salvaged = Salvaged::default();
+    let mut salvaged = Salvaged { extent, ..Salvaged::default() };
     sqlx::query("PRAGMA foreign_keys = OFF").execute(&mut *connection).await?;
     for table in extent.tables() {
         if let Some(columns) = columns(connection, table.name).await? {

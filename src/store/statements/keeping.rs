@@ -63,8 +63,10 @@ statements! {
     MARK_PRUNED = concat!("UPDATE boot SET pruned_to_no = max(pruned_to_no, last_no) FROM \
         (SELECT boot_row, max(throw_no) AS last_no FROM throw WHERE throw_row IN ", chosen!(), " GROUP BY boot_row) AS dropped \
         WHERE boot.boot_row = dropped.boot_row");
+    // Only gaps before all throws that are left: throws of a later gap may still arrive, and would count as deleted.
     DROP_OLD_GAPS = concat!("DELETE FROM gap WHERE boot_row IN (SELECT boot_row FROM throw WHERE throw_row IN ", chosen!(), ") \
-        AND last_no < (SELECT pruned_to_no FROM boot WHERE boot.boot_row = gap.boot_row)");
+        AND last_no < (SELECT throw_no FROM throw WHERE throw.boot_row = gap.boot_row AND throw_row NOT IN ", chosen!(), " \
+        ORDER BY throw_no LIMIT 1)");
     DROP_THROWS = concat!("DELETE FROM throw WHERE throw_row IN ", chosen!());
     DROP_EMPTY_BOOTS = "DELETE FROM boot WHERE boot_row IN (SELECT boot_row FROM boot AS old INDEXED BY boot_emptied \
         WHERE pruned_to_no >= highest_no AND NOT EXISTS (SELECT 1 FROM throw WHERE throw.boot_row = old.boot_row) \

@@ -30,6 +30,7 @@ statements! {
     OPEN_TAIL = "UPDATE boot SET tail_open = 1 WHERE boot_row = ?1";
     COUNTS_FROM_ZERO = "SELECT counts_from_zero FROM machine WHERE machine_row = ?1";
     SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
+    LATEST_START = "SELECT started_at_us FROM throw WHERE boot_row = ?1 ORDER BY throw_no DESC LIMIT 1";
     STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
     // Statements with one row of `?`: see the module `batch`.
     // Throws that are later than all stored ones of their boot and do not move the cursor of their machine. The next number

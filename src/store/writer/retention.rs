@@ -225,8 +225,10 @@ impl Store {
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
         let missing = (settings.low_disk_mib * MIB).saturating_sub(available_bytes);
         if excess > 0 || missing > 0 {
-            // The number of rows is estimated from the mean size of a throw with its trace.
-            let each = (figures.data_bytes / figures.traces.max(1)).max(1);
+            // The number of rows is estimated from the mean size of a throw with its trace; with hardly a trace left, of
+            // one without.
+            let rows = if figures.traces > BATCH { figures.traces } else { figures.throws };
+            let each = (figures.data_bytes / rows.max(1)).max(1);
             let rows = (excess.max(missing) / each + 1).min(BATCH);
             let mut kinds = vec![DroppableRows::traces(sql::MOST_TRACE_BYTES)];
             // If other programs fill the disk, only traces are dropped.

@@ -91,6 +91,11 @@ impl Spool {
             let is_own = repeated && taken.received_at_us == self.received_at_us;
             return Ok(if is_own { Spooled::New(ThrowRow(taken.throw_row)) } else { Spooled::Duplicate });
         }
+        self.store_renumbered(connection, boot).await
+    }
+
+    /// Stores another throw under a number that is taken: under the next number of a separate boot.
+    async fn store_renumbered(&self, connection: &mut SqliteConnection, boot: Boot) -> sqlx::Result<Spooled> {
         let boot_id = format!("{}{RENUMBERED}", self.throw.id.boot_id);
         let again = if let Some(again) = self::boot(connection, boot.machine_row, &boot_id).await? {
             again
@@ -328,7 +333,14 @@ impl Spool {
             && !fill_gap(connection, boot.boot_row, throw_no, self.received_at_us).await?
             && throw_no <= boot.pruned_to_no
         {
-            return Ok(Spooled::Duplicate);
+            // Retention deleted the throw with this number. A throw that was made after all others of its boot is
+            // another one, of a logger that restarted its numbers.
+            let latest = sqlx::query_scalar(sql::LATEST_START).bind(boot.boot_row);
+            let latest: Option<i64> = latest.fetch_optional(&mut *connection).await?;
+            if latest.is_none_or(|latest_us| self.throw.started_at.as_microsecond() <= latest_us) {
+                return Ok(Spooled::Duplicate);
+            }
+            return self.store_renumbered(connection, boot).await;
         }
         self.insert(connection, boot, throw_no).await.map(Spooled::New)
     }
