@@ -1,7 +1,7 @@
 //! Points that open again after the throw, and throws that are reversed midway.
 
 use pointsd::{
-    diagnose::{Cause, SensorChannel, Severity},
+    diagnose::{AlarmState, Cause, MachineState, SensorChannel, Severity},
     throw::{Direction, Throw},
 };
 
@@ -165,4 +165,19 @@ fn a_logger_with_a_small_range_is_told_so() {
     let text = &events[0].text;
     assert!(text.contains("clipped") && text.contains("the measuring range of the logger"), "{text}");
     assert!(!text.contains("cable"), "{text}");
+}
+
+/// A trip stops the motor half-way, before it pushes for long. The next throw closes the points from there.
+#[test]
+fn a_single_throw_that_ends_half_way_needs_no_configured_stroke() {
+    for (seed, voltage) in [(0, Voltage::Published), (1, Voltage::Unknown)] {
+        let mut drive = Drive::after(80, 79_700 + seed, voltage);
+        let events = drive.events(1, State { stroke: 0.5, ..State::SOUND });
+        let [event] = &events[..] else { panic!("{events:#?}") };
+        assert_eq!((event.cause, event.severity), (Cause::IncompleteThrow, Severity::Warning), "{}", event.text);
+        assert_eq!(drive.monitor.state(), MachineState::Warning);
+        let ended: Vec<_> = drive.events(20, State::SOUND).iter().map(|event| (event.cause, event.state)).collect();
+        assert_eq!(ended, [(Cause::IncompleteThrow, AlarmState::ClearedUnacknowledged)]);
+        assert_eq!(drive.events(1, State { position_gain: 0.7, ..State::SOUND }), [], "the throw is as long as usual");
+    }
 }

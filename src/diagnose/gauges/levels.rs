@@ -26,6 +26,9 @@ const UNUSUAL_SD: f64 = 4.0;
 /// Running time and mean current above which a throw is unusual, too: a motor that stalls takes several times its
 /// running current, until a time-out that may be less than twice the normal time.
 const STALLED: [f64; 2] = [1.35, 1.5];
+/// Travel of a throw that ends short of its usual end, as part of the usual travel: far below what scatter, springs and
+/// adjustments do.
+const SHORT_TRAVEL: f64 = 0.8;
 /// Largest change of the travel of a throw that stops where it always stops, as a logarithm.
 const USUAL_TRAVEL: f64 = 0.02;
 
@@ -169,6 +172,16 @@ impl Gauges {
         let is_unusual = (stalls || !(least..most).contains(&longer)) && longer.abs() > UNUSUAL_SD * sd;
         let (usual, _) = self.normal(direction, Gauge::Duration).filter(|_| is_unusual)?;
         Some([features.duration_s?, usual.exp()])
+    }
+
+    /// The travel of a normal throw \[mm\], if that of this throw is much shorter, and its duration too: a position
+    /// sensor with another gain leaves the duration.
+    pub(crate) fn longer_usual_travel_mm(&self, direction: Direction, features: &Features) -> Option<f64> {
+        let change = |gauge: Gauge, value: f64| Some(value.ln() - self.normal(direction, gauge)?.0);
+        let shorter = change(Gauge::Travel, features.travel_mm?)?;
+        let sooner = change(Gauge::Duration, features.duration_s?)?;
+        let is_short = shorter < SHORT_TRAVEL.ln() && sooner < 0.5 * SHORT_TRAVEL.ln();
+        is_short.then(|| features.travel_mm.map(|mm| mm * (-shorter).exp())).flatten()
     }
 
     /// Whether a travel is that of a normal throw.

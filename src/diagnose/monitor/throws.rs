@@ -72,7 +72,10 @@ impl MachineMonitor {
                 *of_current = None;
             }
         }
-        if self.operation.begins_open(&observation) {
+        let is_short = self.usual_stroke_mm(&observation).map(|(travel_mm, stroke_mm)| {
+            observation.to_mut().outcome = Some(Err(Rejection::Incomplete { travel_mm, stroke_mm }));
+        });
+        if self.operation.begins_open(&observation, is_short.is_some()) {
             // Its travel and duration are those of a part of the stroke, which would look like a fault of a sensor.
             let observation = observation.to_mut();
             (observation.began_open, observation.short_of_stroke_mm) = (true, None);
@@ -144,6 +147,15 @@ impl MachineMonitor {
         let change_pct = residual.map(|residual| residual.map(percent).into());
         let events = self.alarms.take_events();
         Verdict { change_pct, baselines_taken, events, ..self.verdict(observation, settings) }
+    }
+
+    /// Travel of a throw that ends short of its usual end, and the usual travel \[mm\]: a single such throw needs no
+    /// configured stroke.
+    fn usual_stroke_mm(&self, observation: &Observation) -> Option<(f64, f64)> {
+        let Observation { direction, ref features, .. } = *observation;
+        let is_judged = observation.has_result() && !observation.is_without_position();
+        let usual_mm = self.instruments.gauges.longer_usual_travel_mm(direction.filter(|_| is_judged)?, features)?;
+        Some((features.travel_mm?, usual_mm))
     }
 
     /// Whether the toe of an obstructed throw is where it always stops: its stroke is not configured.

@@ -346,8 +346,9 @@ impl Operation {
     }
 
     /// Whether the throw moves the toe from where the last one left it open to where that one began. Its short travel
-    /// then shows neither an obstruction nor a fault of the position sensor.
-    pub(crate) fn begins_open(&mut self, throw: &Observation) -> bool {
+    /// then shows neither an obstruction nor a fault of the position sensor. `ends_short`: the duration shows too that
+    /// the throw ends short of its usual end.
+    pub(crate) fn begins_open(&mut self, throw: &Observation, ends_short: bool) -> bool {
         let Features { start_position_mm: start, end_position_mm: end, .. } = throw.features;
         let before = self.left_open_mm.take();
         let ends = start.zip(end).map(|(start, end)| [start, end].map(to_f32));
@@ -361,7 +362,7 @@ impl Operation {
         let begins_open = is_short && before.zip(ends).is_some_and(is_back);
         // Only the motor shows an obstruction: with a wrong gain of the position, each throw would excuse the next one.
         let is_open = matches!(throw.rejection(), Some(Rejection::Reopened { .. } | Rejection::Obstructed { .. }));
-        self.left_open_mm = ends.filter(|_| is_open || is_incomplete && is_stalled);
+        self.left_open_mm = ends.filter(|_| is_open || ends_short || is_incomplete && is_stalled);
         begins_open
     }
 

@@ -38,7 +38,8 @@ static TABLES: [Table; 15] = [
     Table {
         name: "machine",
         key: "machine_row",
-        sound: "(site || machine) NOT GLOB '*[^A-Za-z0-9_-]*' AND octet_length(site || machine) = length(site || machine)",
+        sound: "(site || machine) NOT GLOB '*[^A-Za-z0-9_-]*' AND octet_length(site || machine) = length(site || machine) \
+                AND length(site) BETWEEN 1 AND 64 AND length(machine) BETWEEN 1 AND 64",
     },
     Table {
         name: "boot",
