@@ -144,7 +144,9 @@ impl From<Stored> for History {
         let blocks = blocks.iter().map(|block| (Vector3::from(block.map(f64::from)), length));
         let rest = (Vector3::from(sum) / f64::from(filling.max(1)), filling);
         for (mean, throws) in blocks.chain([rest]) {
-            (0..throws).for_each(|_| history.push(&mean, since.unwrap_or_default()));
+            for _ in 0..throws {
+                history.push(&mean, since.unwrap_or_default());
+            }
         }
         history
     }

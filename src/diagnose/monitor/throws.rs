@@ -46,49 +46,7 @@ impl MachineMonitor {
         let temperature = self.thermometer.read(observation.temperature_c, at);
         let has_temperature = observation.temperature_c.is_some();
         let was_identified = observation.outcome.is_some();
-        let mut observation = Cow::Borrowed(observation);
-        if reversed {
-            // The position is wrong, so neither the estimate nor the direction is known.
-            let observation = observation.to_mut();
-            observation.direction = None;
-            observation.outcome.take_if(|outcome| outcome.is_ok());
-        }
-        if self.follow_names(&observation) {
-            let observation = observation.to_mut();
-            observation.direction = observation.direction.map(Direction::other);
-            if observation.estimate().is_some() {
-                // The coefficients are those of a movement in the other direction.
-                let why = "the logger has probably exchanged the names of the directions".to_owned();
-                observation.outcome = Some(Err(Rejection::NoPosition { sent: "", why }));
-            }
-        }
-        if self.runs_on_at_its_end(&observation) {
-            // The points arrived, and only detection or switch-off failed. The current is not that of the movement
-            // alone.
-            let observation = observation.to_mut();
-            observation.outcome = None;
-            let Features { running_current_a, mean_current_a, charge_as, energy_j, .. } = &mut observation.features;
-            for of_current in [running_current_a, mean_current_a, charge_as, energy_j] {
-                *of_current = None;
-            }
-        }
-        let is_short = self.usual_stroke_mm(&observation).map(|(travel_mm, stroke_mm)| {
-            observation.to_mut().outcome = Some(Err(Rejection::Incomplete { travel_mm, stroke_mm }));
-        });
-        if self.operation.begins_open(&observation, is_short.is_some()) {
-            // Its travel and duration are those of a part of the stroke, which would look like a fault of a sensor.
-            let observation = observation.to_mut();
-            (observation.began_open, observation.short_of_stroke_mm) = (true, None);
-            observation.outcome.take_if(|outcome| outcome.is_ok());
-        }
-        if observation.temperature_c != temperature.celsius {
-            observation.to_mut().temperature_c = temperature.celsius;
-        }
-        if let Some(unusual_run_s) = self.unusual_run_s(&observation) {
-            let observation = observation.to_mut();
-            observation.unusual_run_s = Some(unusual_run_s);
-            observation.outcome.take_if(|outcome| outcome.is_ok());
-        }
+        let observation = self.in_context(observation, reversed, temperature.celsius);
         let observation = &*observation;
         // Taken out of the monitor: the step borrows both while the rest of the monitor changes.
         let (name, mut alarms) = (mem::take(&mut self.name), mem::take(&mut self.alarms));
@@ -149,9 +107,64 @@ impl MachineMonitor {
         Verdict { change_pct, baselines_taken, events, ..self.verdict(observation, settings) }
     }
 
+    /// The throw as the earlier throws of the machine show it: `reversed` if its position is wrong, with the temperature
+    /// `celsius`, its real direction, and without what a throw that is no whole movement does not show.
+    fn in_context<'a>(
+        &mut self,
+        observation: &'a Observation,
+        reversed: bool,
+        celsius: Option<f64>,
+    ) -> Cow<'a, Observation> {
+        let mut observation = Cow::Borrowed(observation);
+        if reversed {
+            // The position is wrong, so neither the estimate nor the direction is known.
+            let observation = observation.to_mut();
+            observation.direction = None;
+            observation.outcome.take_if(|outcome| outcome.is_ok());
+        }
+        if self.follow_names(&observation) {
+            let observation = observation.to_mut();
+            observation.direction = observation.direction.map(Direction::other);
+            if observation.estimate().is_some() {
+                // The coefficients are those of a movement in the other direction.
+                let why = "the logger has probably exchanged the names of the directions".to_owned();
+                observation.outcome = Some(Err(Rejection::NoPosition { sent: "", why }));
+            }
+        }
+        if self.runs_on_at_its_end(&observation) {
+            // The points arrived, and only detection or switch-off failed. The current is not that of the movement
+            // alone.
+            let observation = observation.to_mut();
+            observation.outcome = None;
+            let Features { running_current_a, mean_current_a, charge_as, energy_j, .. } = &mut observation.features;
+            for of_current in [running_current_a, mean_current_a, charge_as, energy_j] {
+                *of_current = None;
+            }
+        }
+        let short = self.short_of_usual_mm(&observation);
+        if let Some((travel_mm, stroke_mm)) = short {
+            observation.to_mut().outcome = Some(Err(Rejection::Incomplete { travel_mm, stroke_mm }));
+        }
+        if self.operation.begins_open(&observation, short.is_some()) {
+            // Its travel and duration are those of a part of the stroke, which would look like a fault of a sensor.
+            let observation = observation.to_mut();
+            (observation.began_open, observation.short_of_stroke_mm) = (true, None);
+            observation.outcome.take_if(|outcome| outcome.is_ok());
+        }
+        if observation.temperature_c != celsius {
+            observation.to_mut().temperature_c = celsius;
+        }
+        if let Some(unusual_run_s) = self.unusual_run_s(&observation) {
+            let observation = observation.to_mut();
+            observation.unusual_run_s = Some(unusual_run_s);
+            observation.outcome.take_if(|outcome| outcome.is_ok());
+        }
+        observation
+    }
+
     /// Travel of a throw that ends short of its usual end, and the usual travel \[mm\]: a single such throw needs no
     /// configured stroke.
-    fn usual_stroke_mm(&self, observation: &Observation) -> Option<(f64, f64)> {
+    fn short_of_usual_mm(&self, observation: &Observation) -> Option<(f64, f64)> {
         let Observation { direction, ref features, .. } = *observation;
         let is_judged = observation.has_result() && !observation.is_without_position();
         let usual_mm = self.instruments.gauges.longer_usual_travel_mm(direction.filter(|_| is_judged)?, features)?;

@@ -359,7 +359,9 @@ mod tests {
                 .map(|k| 0.01 * (100.0 * crest(k) + 2.0 * rng.sample::<f64, _>(StandardNormal)).round())
                 .collect();
             false_alarms += u32::from(clipping(&samples, 1e-3).is_err());
-            samples.iter_mut().for_each(|i| *i = i.min(19.0));
+            for amperes in &mut samples {
+                *amperes = amperes.min(19.0);
+            }
             assert!(matches!(clipping(&samples, 1e-3), Err(Rejection::Clipped { .. })));
         }
         assert_eq!(false_alarms, 0);

@@ -225,9 +225,8 @@ impl Store {
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
         let missing = (settings.low_disk_mib * MIB).saturating_sub(available_bytes);
         if excess > 0 || missing > 0 {
-            // The number of rows is estimated from the mean size of a throw with its trace; with hardly a trace left, of
-            // one without.
-            let rows = if figures.traces > BATCH { figures.traces } else { figures.throws };
+            // The number of rows is estimated from the mean size of a throw with its trace, or without one if none is left.
+            let rows = if figures.traces > 0 { figures.traces } else { figures.throws };
             let each = (figures.data_bytes / rows.max(1)).max(1);
             let rows = (excess.max(missing) / each + 1).min(BATCH);
             let mut kinds = vec![DroppableRows::traces(sql::MOST_TRACE_BYTES)];
