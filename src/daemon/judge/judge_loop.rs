@@ -8,13 +8,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use jiff::{SignedDuration, Timestamp};
+use jiff::SignedDuration;
 use tokio::{
     sync::{broadcast, mpsc},
     time,
 };
 
-use super::{Batch, Judge, budget::Budget, commands::PendingCommand, monitors::TICK};
+use super::{
+    Batch, Judge, budget::Budget, commands::PendingCommand, daemon_alarms::PendingDaemonAlarm, monitors::TICK,
+};
 use crate::{
     bus::Outlet,
     daemon::{
@@ -23,10 +25,10 @@ use crate::{
         shared::Shared,
         supervision::{heartbeat::TaskName, peers::Peers, status::NAMED},
     },
-    diagnose::{AlarmEvent, Away, Command, Irregularity, MachineMonitor, Missing},
-    store::{ALL_MACHINES, Gap, Judgement, Outcome, StoreError, seldom},
+    diagnose::{Away, Irregularity, MachineMonitor, Missing},
+    store::{Gap, Judgement, Outcome, StoreError, seldom},
     throw::MachineId,
-    wire::{self, Alarm, Kind, Reply},
+    wire::{self, Alarm, Kind},
 };
 
 /// Largest number of changed monitors in one transaction.
@@ -46,29 +48,6 @@ const PAUSE: Duration = Duration::from_millis(500);
 /// earlier, after it removed its ballast file or reconnected. A longer silence would look like health.
 const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 
-/// An alarm event about the daemon itself that is not stored yet.
-struct PendingDaemonAlarm {
-    outcome: Outcome,
-    raised: Instant,
-    /// Whether it was published already.
-    published: bool,
-}
-
-impl PendingDaemonAlarm {
-    /// Adds itself to the queue. It replaces the event before it, if that is of the same alarm and not its raise: in a
-    /// long outage the text of an alarm may change every ten minutes.
-    fn queue(self, queue: &mut VecDeque<Self>) {
-        let is_replaced = |event: &AlarmEvent| {
-            let is_same = |new: &AlarmEvent| (new.cause, new.raised_at) == (event.cause, event.raised_at);
-            event.event_no > 1 && self.outcome.events.iter().any(is_same)
-        };
-        if queue.back().is_some_and(|last| last.outcome.events.iter().all(is_replaced)) {
-            queue.pop_back();
-        }
-        queue.push_back(self);
-    }
-}
-
 /// Channels and handles to the other tasks of the daemon.
 pub(crate) struct Links {
     pub(crate) outlet: Outlet,
@@ -78,11 +57,11 @@ pub(crate) struct Links {
 }
 
 pub(crate) struct JudgeLoop {
-    shared: Arc<Shared>,
-    judge: Judge,
+    pub(super) shared: Arc<Shared>,
+    pub(super) judge: Judge,
     links: Links,
     /// The name of the daemon in the form of a machine's, for alarms about the daemon itself.
-    own_machine: MachineId,
+    pub(super) own_machine: MachineId,
     /// Watched daemons that were away at the last tick, and whether this daemon itself had a link.
     away: Option<(Vec<MachineId>, bool)>,
     /// Number of quarantined messages, and time, when the quarantine was last read for the list of refused machines.
@@ -90,7 +69,7 @@ pub(crate) struct JudgeLoop {
     /// Unstored alarm events about the daemon itself: at most two of each alarm, its raise and its last event.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
     /// Rate limit of commands.
-    budget: Budget,
+    pub(super) budget: Budget,
 }
 
 impl JudgeLoop {
@@ -228,7 +207,7 @@ impl JudgeLoop {
     }
 
     /// Stores an outcome and notifies the publisher of its events; returns whether it is stored.
-    async fn record(&mut self, outcome: Outcome) -> Result<bool, StoreError> {
+    pub(super) async fn record(&mut self, outcome: Outcome) -> Result<bool, StoreError> {
         self.record_all(Arc::new([outcome])).await
     }
 
@@ -413,7 +392,7 @@ impl JudgeLoop {
         status.edit().refused = refused.take(NAMED).collect();
     }
 
-    fn update_report(&mut self) {
+    pub(super) fn update_report(&mut self) {
         let fleet_counts = self.judge.monitors.fleet_counts(&self.own_machine);
         let loggers = self.shared.loggers.borrow().alive.clone();
         let silent = loggers.iter().filter(|machine| !self.judge.monitors.knows(machine));
@@ -480,72 +459,6 @@ impl JudgeLoop {
         }
     }
 
-    async fn answer_command(&mut self, pending: PendingCommand) -> Result<(), StoreError> {
-        let PendingCommand { machine, command, reply } = pending;
-        // While the database accepts no writes, commands may wait for hours. The operator may have given them up.
-        if reply.is_closed() {
-            tracing::warn!(%machine, command = wire::json(&command), "operator's command dropped: its reply was a time-out");
-            return Ok(());
-        }
-        let (config, now) = (self.judge.config(), clock::now());
-        let applied = match self.budget.take(clock::monotonic()) {
-            Err(wait) => Err(format!("too many commands at once: retry in {} s", wait.as_secs() + 1)),
-            Ok(()) => self.apply_command(&machine, &command, now, &config).await?,
-        };
-        let done = applied.is_ok();
-        let (Ok(text) | Err(text)) = applied;
-        let answer = Reply { done, text, monitor: config.monitor.as_machine().to_string() };
-        // Fails if the operator stopped waiting.
-        let _ = reply.send(answer);
-        Ok(())
-    }
-
-    /// Applies a command; returns a confirmation for the operator, or the reason why the command is refused.
-    async fn apply_command(
-        &mut self,
-        machine: &MachineId,
-        command: &Command,
-        now: Timestamp,
-        config: &Config,
-    ) -> Result<Result<String, String>, StoreError> {
-        let needs_throws = !matches!(command, Command::Ack { .. } | Command::Shelve { .. } | Command::Unshelve { .. });
-        if needs_throws && (machine.machine.as_str() == ALL_MACHINES || *machine == self.own_machine) {
-            let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
-            return Ok(Err(text));
-        }
-        if *machine == self.own_machine && !self.judge.monitors.knows(machine) {
-            return Ok(Err("this daemon has no alarm about itself".to_owned()));
-        }
-        if matches!(command, Command::Retire { .. }) && self.shared.loggers.borrow().alive.contains(machine) {
-            let text =
-                format!("the logger of {machine} is connected: switch it off first, as its next throw would undo this");
-            return Ok(Err(text));
-        }
-        let applied = self.judge.monitors.apply_command(machine, command, now, &config.diagnosis);
-        let (outcome, confirmation) = match applied {
-            Ok(applied) => applied,
-            Err(reason) => return Ok(Err(reason)),
-        };
-        let is_stored = self.record(outcome).await?;
-        self.update_report();
-        if !is_stored {
-            self.judge.monitors.store_again(machine);
-            let text = "the database did not store the command. It may hold until the next start only, and is missing in \
-                        operator_commands: look in the log";
-            return Ok(Err(text.to_owned()));
-        }
-        tracing::info!(%machine, command = wire::json(command), "operator's command applied");
-        // The logger may have made throws before the repair that it could not send yet.
-        let late = if matches!(command, Command::Rebaseline { .. }) && self.judge.monitors.may_send_undated(machine) {
-            ". Throws that the logger made before this command and sends later may be learned too, as it has not yet \
-             sent two throws as they were made, from which the difference of the clocks is known. If there are any, \
-             repeat the command when they have arrived"
-        } else {
-            ""
-        };
-        Ok(Ok(confirmation + late))
-    }
-
     /// Logs an outcome that the database rejects, and logs and counts its alarm events.
     fn log_lost(&self, Outcome { machine, events, .. }: &Outcome, problem: &str) {
         seldom!(error, %machine, problem, "the database rejects the change of a monitor: it is LOST");
@@ -573,32 +486,4 @@ fn is_served(config: &Config, machine: &MachineId) -> bool {
 /// Whether throws of a machine are judged. A monitor with a reserved name is that of the daemon or of a site.
 fn is_judged(judge: &Judge, config: &Config, machine: &MachineId) -> bool {
     judge.monitors.knows(machine) && config.monitor.reserves(machine).is_none()
-}
-
-#[cfg(test)]
-mod tests {
-    use jiff::SignedDuration;
-
-    use super::*;
-    use crate::{
-        daemon::judge::monitors::Monitors,
-        diagnose::{Settings, Severity},
-    };
-
-    #[test]
-    fn a_long_outage_leaves_the_raise_and_the_last_event_of_an_alarm() {
-        let (mut monitors, mut queue) = (Monitors::default(), VecDeque::new());
-        let own = MachineId::new("north", "pointsd").unwrap();
-        let mut now = Timestamp::UNIX_EPOCH;
-        for text in ["a", "b", "c", "d"] {
-            now += SignedDuration::from_mins(11);
-            let trouble = Some((Severity::Critical, text));
-            let update = |monitor: &mut MachineMonitor| monitor.trouble(trouble, now, &Settings::default());
-            let outcome = monitors.update(&own, now, update).unwrap();
-            PendingDaemonAlarm { outcome, raised: clock::monotonic(), published: true }.queue(&mut queue);
-        }
-        let events = queue.iter().flat_map(|pending| &pending.outcome.events);
-        let left: Vec<_> = events.map(|event| (event.event_no, event.text.as_str())).collect();
-        assert_eq!(left, [(1, "a"), (4, "d")]);
-    }
 }

@@ -1,7 +1,9 @@
 //! The judge: identifies pending throws, diagnoses them in order, and commits the judgements.
 
+mod answer;
 pub(super) mod budget;
 pub(super) mod commands;
+mod daemon_alarms;
 pub(super) mod health;
 pub(super) mod identify;
 pub(super) mod judge_loop;

@@ -28,7 +28,9 @@ macro_rules! export {
              supply_v, anti_alias_hz, coalesce(quality, 'pending') AS quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, \
              b0_a1_cov, b0_a0_cov, a1_a0_cov, b0_pct, a1_pct, a0_pct, a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, \
              fit_pct, duration_s, release_s, peak_current_a, mean_current_a, running_current_a, charge_as, energy_j, \
-             travel_mm, start_position_mm, end_position_mm, estimate.state AS state, started_at_us \
+             travel_mm, start_position_mm, end_position_mm, quiet_current_a, resistance_ohm, back_emf_v_s_per_rad, \
+             no_load_speed_rad_per_s, start_delay_s, start_gain, iterations, start_s, end_s, estimate.state AS state, \
+             started_at_us \
              FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
              LEFT JOIN estimate USING (throw_row) \
              WHERE ", $condition, " AND (started_at_us, throw_row) > (?3, ?4) AND started_at_us < ?5 \
