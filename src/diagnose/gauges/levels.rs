@@ -177,11 +177,11 @@ impl Gauges {
     /// The travel of a normal throw \[mm\], if that of this throw is much shorter, and its duration too: a position
     /// sensor with another gain leaves the duration.
     pub(crate) fn longer_usual_travel_mm(&self, direction: Direction, features: &Features) -> Option<f64> {
-        let change = |gauge: Gauge, value: f64| Some(value.ln() - self.normal(direction, gauge)?.0);
-        let shorter = change(Gauge::Travel, features.travel_mm?)?;
-        let sooner = change(Gauge::Duration, features.duration_s?)?;
+        let (usual, _) = self.normal(direction, Gauge::Travel)?;
+        let (usual_duration, _) = self.normal(direction, Gauge::Duration)?;
+        let [shorter, sooner] = [features.travel_mm?.ln() - usual, features.duration_s?.ln() - usual_duration];
         let is_short = shorter < SHORT_TRAVEL.ln() && sooner < 0.5 * SHORT_TRAVEL.ln();
-        is_short.then(|| features.travel_mm.map(|mm| mm * (-shorter).exp())).flatten()
+        is_short.then(|| usual.exp())
     }
 
     /// Whether a travel is that of a normal throw.
