@@ -209,8 +209,8 @@ impl MachineMonitor {
     }
 
     /// Counts the throws with a toe position of a machine whose throws had none. Their durations end with the arrival of
-    /// the toe, and not with the motor, so they cannot be compared with earlier ones: after [`FITTED_IN_A_ROW`] of them
-    /// a new baseline starts. Returns the command that does this. Call it before the throw is observed.
+    /// the toe, and not with the motor, so they cannot be compared with earlier ones: after five of them in a row a
+    /// new baseline starts. Returns the command that does this. Call it before the throw is observed.
     pub fn fitted(&mut self, throw: &Observation) -> Option<Command> {
         if self.maintenance.is_some() || !throw.has_result() {
             return None;
